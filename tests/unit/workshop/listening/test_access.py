@@ -40,6 +40,14 @@ def focused(browser: Driven) -> str:
     return str(browser.run("const e = document.activeElement; return `${e.tagName} ${e.type || ''} ${e.name || ''}`"))
 
 
+def begin(browser: Driven, port: int, query: str = "") -> None:
+    """Open the test, and its first page."""
+    browser.open(f"http://127.0.0.1:{port}/{query}")
+    browser.until("document.getElementById('next')")
+    browser.click("#next")
+    browser.until(f"{INDEX} === 0")
+
+
 def answered(browser: Driven, kind: str) -> None:
     """Answer a page with keys alone."""
     if kind == "consent":
@@ -120,10 +128,7 @@ def test_ratings_survive_a_reload_and_half_a_sound_is_not_enough(tmp_path: Path)
     test = made(tmp_path, [page])
     port = free_port()
     with served(test, port), driven(1280) as browser:
-        browser.open(f"http://127.0.0.1:{port}/")
-        browser.until("document.getElementById('next')")
-        browser.click("#next")
-        browser.until(f"{INDEX} === 0")
+        begin(browser, port)
         browser.run("""
             for (const [k, input] of main.querySelectorAll('input[type=range]').entries()) {
               input.value = 10 * k + 5; input.dispatchEvent(new Event('input'));
@@ -158,10 +163,7 @@ def test_a_listener_goes_on_when_no_play_is_left(tmp_path: Path, kind: str) -> N
     test = made(tmp_path, [{"type": kind, "pairs": {"pluck": ["near", "far"]}, "plays": 1, "listen": 1.0}])
     port = free_port()
     with served(test, port), driven(1280) as browser:
-        browser.open(f"http://127.0.0.1:{port}/?quick=1")
-        browser.until("document.getElementById('next')")
-        browser.click("#next")
-        browser.until(f"{INDEX} === 0")
+        begin(browser, port, "?quick=1")
         browser.click(".choice input")
         for slot in [1] if kind == "afc" else browser.run("return step.slots"):
             browser.click("#next")
@@ -182,10 +184,7 @@ def test_a_number_that_cannot_be_read_is_not_passed_over(tmp_path: Path) -> None
     test = made(tmp_path, [{"type": "questionnaire", "questions": [age]}, *fakes.ALL[-3:-2]])
     port = free_port()
     with served(test, port), driven(1280) as browser:
-        browser.open(f"http://127.0.0.1:{port}/?quick=1&language=en")
-        browser.until("document.getElementById('next')")
-        browser.click("#next")
-        browser.until(f"{INDEX} === 0")
+        begin(browser, port, "?quick=1&language=en")
         for text, told in [("3-4", "Please write a number."), ("3", "values.age: 3 is not a number from 5 to 120")]:
             browser.run("const [i] = document.getElementsByName('age'); i.value = ''; i.focus(); return 1")
             browser.press(*text)
@@ -206,10 +205,7 @@ def test_both_ends_of_a_scale_can_be_given(tmp_path: Path, low: float, high: flo
     test = made(tmp_path, [{"type": "rating", "scales": scales, "listen": 0.0}])
     port = free_port()
     with served(test, port), driven(1280) as browser:
-        browser.open(f"http://127.0.0.1:{port}/?quick=1")
-        browser.until("document.getElementById('next')")
-        browser.click("#next")
-        browser.until(f"{INDEX} === 0")
+        begin(browser, port, "?quick=1")
         for slot in browser.run("return step.slots"):
             browser.run(f"sounds.play('{slot}'); sounds.stop(); return 1")
         for key, name in [("Home", "s0"), ("End", "s1")]:

@@ -253,7 +253,7 @@ def test_training_on_a_staircase_stays_at_its_start(tmp_path: Path) -> None:
     assert session.page.type == "finish"
 
 
-def test_names_are_one_line_of_sixty_characters() -> None:
+def test_names_are_one_line_of_two_hundred_characters() -> None:
     assert printable(" a\n\x1b b\t" + "c" * 300) == "a b " + "c" * 196
     assert listener_of({"listener": "\n", "token": "0123456789"}) == "01234567"
     assert listener_of({"listener": " x ", "token": "0"}) == "x"
