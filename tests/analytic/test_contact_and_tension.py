@@ -235,7 +235,7 @@ class TestBow:
 @pytest.mark.slow
 @pytest.mark.parametrize("points", [1, 4])
 def test_a_stiff_spring_on_a_string_stops_it(tmp_path: Path, points: int) -> None:
-    """It stops an ideal string at x: c / 2 (L - x). Without R of the modes left out, L / (pi^2 T N), it were sharp."""
+    """It stops an ideal string at x: c / 2 (L - x). Without R of the modes left out it would be sharp."""
     original = tw.list_instruments()["monochord"]
     (tmp_path / "instrument.yaml").write_text((original / "instrument.yaml").read_text())
     (tmp_path / "body.csv").write_text("f_Hz,Q,modal_mass,bridge\n9000,30,1e4,1\n")

@@ -94,15 +94,18 @@ def build(seed, n_strings, body_dofs, complex_body, yielding, extra, dt, springs
 
 
 def in_series(laws: list[Rigid | SpringDashpot], residual: np.ndarray) -> list[Rigid | SpringDashpot]:
-    """Put springs in series with the residual compliance that they load: k/(1 + k R) and r/(1 + k R)^2."""
-    stiffness = np.array([0.0 if isinstance(law, Rigid) else law.stiffness for law in laws])
-    out: list[Rigid | SpringDashpot] = []
-    for law, k, moved in zip(laws, stiffness, residual @ stiffness, strict=True):
-        if isinstance(law, SpringDashpot) and k > 0 and moved > 0:
-            out.append(SpringDashpot(k / (1 + moved), law.damping / (1 + moved) ** 2))
-        else:
-            out.append(law)
-    return out
+    """Put springs in series with the residual compliance that they load: k u and r u^2, (1 + R K) u = 1.
+
+    The law is that of `physics.coupling.connections`; `test_springs_in_series.py` compares it with assembled systems.
+    """
+    k = np.array([0.0 if isinstance(law, Rigid) else law.stiffness for law in laws])
+    loaded = np.outer(k > 0, k > 0) * residual * k
+    shares = np.linalg.solve(np.eye(k.size) + loaded, np.ones(k.size))
+    shares = np.where((shares > 0) & (shares <= 1), shares, 1 / (1 + np.diag(loaded)))
+    return [
+        law if isinstance(law, Rigid) else SpringDashpot(law.stiffness * u, law.damping * u**2)
+        for law, u in zip(laws, shares, strict=True)
+    ]
 
 
 def instruments(max_strings=40):

@@ -388,8 +388,8 @@ def _warnings(report: dict[str, Any]) -> list[str]:
         for name, force in report["forces_at_rest"].items()
     ]
     doubts += [
-        f"{'body' if name == 'body' else f'string {name}'}: its plugin's `basis` gives other modes when it is asked "
-        "again: renders need not be alike, and these figures are those of one of them"
+        f"{'body' if name == 'body' else f'string {name}'}: its plugin's `basis` gives other modes when it is called "
+        "again: two renders may differ, and the figures here hold for one call"
         for name in report["changing_bases"]
     ]
     for name, row in report["strings"].items():

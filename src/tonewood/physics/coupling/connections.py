@@ -9,6 +9,10 @@ that its power is f g'. Over a step of length h each linear law reads
     rigid, residual compliance R       S = 2 A R A^T,        gamma = 1       (f = -(Z + 2R)^+ (g_u + g))
     spring k and dashpot r             S = 1/alpha,          gamma = beta/alpha,   alpha, beta = k/2 +- r/h
 
+The residual compliance R of the springs' gaps acts in series, f = -(K + r s) (g + R f). To first order in s, and for
+gaps that move alike, this is a law of g alone with k u and r u^2, where (I + R K) u = 1; for one spring
+u = 1 / (1 + k R). R between springs and rigid connections is left out.
+
 With g+ = g_u + Z f, Z = A (port compliance over one step) A^T, the corrective force of Udwadia and Kalaba is
 f = -(Z + S)^+ (g_u + gamma g - (1 + gamma) b); ^+ is the pseudo-inverse, so redundant constraints are legal.
 For passive components no law here can create energy, whatever the step, stiffness or force: the work of f over a
@@ -84,9 +88,8 @@ class SpringDashpot:
         if not (self.stiffness >= 0.0 and self.damping >= 0.0):
             raise ValueError("stiffness and damping of a connection must not be negative")
 
-    def in_series(self, residual: float) -> SpringDashpot:
-        """Return the law of the gap without the displacement of its residual compliance (m/N)."""
-        share = 1 / (1 + self.stiffness * residual)
+    def softened(self, share: float) -> SpringDashpot:
+        """Return the law of a gap of which the spring and the dashpot see a share, with their energy and loss."""
         return replace(self, stiffness=self.stiffness * share, damping=self.damping * share**2)
 
 

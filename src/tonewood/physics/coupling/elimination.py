@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -52,11 +52,16 @@ class GapCompliance:
         m = len(self.layout.connections)
         return np.asarray(np.bincount(self.layout.joints[1], each, m), dtype=np.float64)
 
-    def residual_times(self, forces: Floats) -> Floats:
-        """(m,) m, residual compliance times forces (m,) N on the gaps."""
-        rows, columns = self.layout.entries
+    def residual_among(self, places: Sequence[int]) -> Floats:
+        """(k, k) m/N, residual compliance among k of the gaps."""
+        index = np.full(len(self.layout.connections), -1)
+        index[places] = np.arange(len(places))
+        rows, columns = (index[ends] for ends in self.layout.entries)
         each = np.concatenate([np.zeros(0), *(c.residual.ravel() for c in self.compiled)])
-        return np.asarray(np.bincount(rows, each * forces[columns], len(forces)), dtype=np.float64)
+        among = (rows >= 0) & (columns >= 0)
+        out = np.zeros((len(places), len(places)))
+        np.add.at(out, (rows[among], columns[among]), each[among])
+        return out
 
     def in_parts(self, laws: LinearLaws) -> InverseInParts | None:
         """Invert the compliance of linear connections in parts; None where there are few, or no parts."""
@@ -171,18 +176,20 @@ class Elimination:
 
     @cached_property
     def springs_in_series(self) -> Mapping[int, SpringDashpot]:
-        """Place -> law of each spring whose gap has residual compliance, in series with it.
+        """Place -> law of each spring whose gap has residual compliance R, in series with it.
 
-        The force that springs of near gaps share moves each of them: sum_i R_ji k_i / k_j stands for R of gap j.
+        Where the gaps of all springs are alike, (I + R K) u = 1 gives the share u of each that its spring sees. A share
+        outside (0, 1] tells that they are not alike: then R of the other gaps is left out.
         """
         laws = {j: self.connections[j].law for j in np.flatnonzero(self.linear.active & ~self.linear.rigid).tolist()}
         springs = {j: law for j, law in laws.items() if isinstance(law, SpringDashpot) and law.stiffness > 0.0}
         if not springs:
             return {}
-        stiffness = np.zeros(len(self.connections))
-        stiffness[list(springs)] = [law.stiffness for law in springs.values()]
-        moved = self.gap.residual_times(stiffness)
-        return {j: law.in_series(moved[j] / law.stiffness) for j, law in springs.items() if moved[j] > 0.0}
+        softened = self.gap.residual_among(list(springs)) * [law.stiffness for law in springs.values()]
+        shares = np.linalg.solve(np.eye(len(springs)) + softened, np.ones(len(springs)))
+        shares = np.where((shares > 0.0) & (shares <= 1.0), shares, 1 / (1 + softened.diagonal()))
+        pairs = zip(springs.items(), shares.tolist(), strict=True)
+        return {j: law.softened(share) for (j, law), share in pairs if share < 1.0}
 
     def _solved(self) -> LinearSolve:
         laws = self.linear.changed(self.springs_in_series, self.dt)

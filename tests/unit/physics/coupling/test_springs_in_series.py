@@ -58,6 +58,18 @@ def test_springs_of_points_that_move_alike_are_one_spring() -> None:
     assert pole(joined((2e3, 0.4), (3e3, 0.6))) == pytest.approx(pole(joined((5e3, 1.0))), rel=1e-9)
 
 
+def test_a_stiff_spring_far_away_does_not_soften_a_weak_one() -> None:
+    """Two modes with a point each, which R of the modes left out joins by a hundredth; k R is 1000 and 0.01."""
+    squares, k, residual = np.array([1e4, 9e4]), np.array([1e7, 1e2]), R * np.array([[1.0, 0.01], [0.01, 1.0]])
+    basis = ModalBasis.real(np.sqrt(squares), [0.0, 0.0], {"p0": [1.0, 0.0], "p1": [0.0, 1.0]}, residual=residual)
+    links = [Connection(f"s{i}", (Term("a", f"p{i}"),), SpringDashpot(float(k[i]))) for i in range(2)]
+    system = System.build({"a": basis}, links, dt=DT)
+    held = np.diag(squares) + np.linalg.inv(np.diag(1 / k) + residual)  # both springs behind R, assembled
+    springs = [law.stiffness for law in system.elimination.springs_in_series.values()]
+    np.testing.assert_allclose(np.linalg.eigvalsh(np.diag(squares + springs)), np.linalg.eigvalsh(held), rtol=0.02)
+    assert springs[1] == pytest.approx(100 / 1.01, rel=0.02)
+
+
 @pytest.mark.parametrize("stepper", [NumpyStepper, KernelStepper])
 def test_the_account_closes(stepper: type[NumpyStepper] | type[KernelStepper]) -> None:
     system = joined((2e3, 0.4), (3e3, 0.6))
