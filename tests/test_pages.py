@@ -214,6 +214,14 @@ def test_equations_are_plain_text(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_tables_are_whole(name: str) -> None:
+    """A row after an empty line belongs to no table: its bars would stand on the page."""
+    text = _BLOCK.sub("", (ROOT / name).read_text(encoding="utf-8"))
+    for table in re.findall(r"(?:^\|.*\n)+", f"{text}\n", re.MULTILINE):
+        assert re.match(r"\|.*\n\|[ :|-]+\n", table), table.splitlines()[0]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_commands_in_sentences_exist(name: str) -> None:
     """Names of commands, options and scripts in the text."""
     known = {
