@@ -5,6 +5,7 @@ Signals are float64 of shape (n, channels), 1.0 is full scale.
 
 from __future__ import annotations
 
+import cmath
 import math
 from fractions import Fraction
 from functools import cache
@@ -91,6 +92,20 @@ def loudest(audio: Floats, fs: int, window: float = BLOCK) -> float:
     total = np.cumsum(np.pad(power, (1, 0)))
     largest = float(np.max(total[block:] - total[:-block])) / block
     return -0.691 + 10.0 * math.log10(largest) if largest > 0.0 else -math.inf
+
+
+def sine_loudness(freq: float, channels: int = 1) -> float:
+    """Loudness of a long sine of amplitude 1 in each channel, LUFS: that of K-weighting at its frequency.
+
+        L = -0.691 + 10 log10( channels |H(f)|^2 / 2 )
+
+    freq : Hz, below half of `METER_FS`.
+    """
+    z = cmath.exp(-2j * math.pi * freq / METER_FS)
+    gain = math.prod(
+        abs((b0 + b1 * z + b2 * z**2) / (a0 + a1 * z + a2 * z**2)) for b0, b1, b2, a0, a1, a2 in _K_WEIGHTING
+    )
+    return -0.691 + 10.0 * math.log10(channels * gain**2 / 2.0)
 
 
 def true_peak(audio: Floats) -> float:

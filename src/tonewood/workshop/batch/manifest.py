@@ -18,6 +18,7 @@ from pydantic_core import PydanticCustomError
 
 from tonewood.errors import TonewoodError, together
 from tonewood.performance.score.note import Note
+from tonewood.sound.level.loudness import sine_loudness
 from tonewood.sound.render.options import RenderOptions
 from tonewood.support.params import described, quantity
 from tonewood.support.validation_messages import all_messages, first_message
@@ -27,6 +28,7 @@ from tonewood.workshop.batch.pages import (
     TRIALS,
     AnyPage,
     HtmlPage,
+    LevelPage,
     PairPage,
     SoundPage,
     StaircasePage,
@@ -370,6 +372,20 @@ class Manifest(Section):
         return RenderSettings.model_validate(data)
 
 
+def misfits_of_tones(manifest: Manifest) -> Iterator[Misfit]:
+    """Tones of level pages that files at this rate, and of this loudness, cannot hold."""
+    settings = manifest.stimuli
+    for index, page in enumerate(manifest.pages):
+        if not isinstance(page, LevelPage):
+            continue
+        if page.freq >= 0.5 * settings.fs:
+            reason = f"is {page.freq:g} Hz; less than half of stimuli.fs, {settings.fs} Hz, is wanted"
+            yield f"pages.{index}.freq", reason
+        elif (most := sine_loudness(page.freq, settings.channels)) < settings.loudness.target_lufs:
+            reason = f"a sine of {page.freq:g} Hz at full scale has {most:.1f} LUFS, and stimuli.loudness asks for more"
+            yield f"pages.{index}.freq", reason
+
+
 def misfits_of_vary(vary: Mapping[str, Variation]) -> Iterator[Misfit]:
     """Paths of `vary` that name a note, but none of its numbers."""
     for path in vary:
@@ -394,7 +410,7 @@ def load_manifest(path: str | os.PathLike[str]) -> Manifest:
     manifest = check_manifest(load_yaml(path, error=ManifestError), file=Path(path))
     taken = [name for name in manifest.factors if name in ANSWER_COLUMNS]  # tests of earlier versions may have them
     reason = "is not free as the name of a factor: it is a column of the table of answers"
-    raise_misfits([("factors", f"{name} {reason}") for name in taken], Path(path))
+    raise_misfits([*[("factors", f"{name} {reason}") for name in taken], *misfits_of_tones(manifest)], Path(path))
     return manifest
 
 

@@ -67,10 +67,12 @@ def write_outputs(
 def _subject(manifest: Manifest, files: Sequence[SoundFile]) -> Subject:
     settings = manifest.stimuli
     loudness = [f.lufs for f in files if f.lufs is not None]
+    level = settings.loudness
+    target = "" if level.method == "none" else f", {level.target_lufs:g} LUFS"
     facts = {
         "format": f"WAV, {settings.fs} Hz, {settings.channels} channels, {settings.subtype}",
         "length": f"{sum(f.frames for f in files) / settings.fs:.1f} s in all",
-        "loudness": f"{settings.loudness.method}, {settings.loudness.target_lufs:g} LUFS",
+        "loudness": f"{level.method}{target}",
     }
     if loudness:
         facts["measured"] = f"{min(loudness):.1f} to {max(loudness):.1f} LUFS (BS.1770)"

@@ -105,8 +105,9 @@ def _details(test: ListeningTest, page: pages.AnyPage, language: str) -> dict[st
             ]
         }
     if isinstance(page, pages.LevelPage):
-        target = test.manifest.stimuli.loudness.target_lufs
-        tone = words["level_tone"].replace("{freq}", f"{page.freq:g}").replace("{lufs}", f"{target:g}")
+        loudness = test.manifest.stimuli.loudness
+        target, key = loudness.target_lufs, "level_tone_alone" if loudness.method == "none" else "level_tone"
+        tone = words[key].replace("{freq}", f"{page.freq:g}").replace("{lufs}", f"{target:g}")
         parts = [words["level_spl"].replace("{spl}", f"{page.spl_db:g}")] if page.spl_db is not None else []
         return {"notes": [tone, *parts, words["level_headphones"]], "measured": page.measured}
     if page.type == "consent":

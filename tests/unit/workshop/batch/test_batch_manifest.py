@@ -541,6 +541,20 @@ def test_a_factor_is_not_called_as_a_column_of_the_answers(tmp_path: Path) -> No
     assert check_manifest(data).factors.keys() == {"page", "value", "pages"}  # a test that was answered is read
 
 
+@pytest.mark.parametrize(
+    ("freq", "stimuli", "reason"),
+    [
+        (4000.0, {"fs": 8000}, r"is 4000 Hz; less than half of stimuli.fs, 8000 Hz, is wanted"),
+        (50.0, {"loudness": {"target_lufs": -5.0}}, r"a sine of 50 Hz at full scale has -7.6 LUFS"),
+    ],
+)
+def test_a_tone_that_files_cannot_hold_is_refused(tmp_path: Path, freq: float, stimuli: dict, reason: str) -> None:
+    pages = [{"type": "level", "freq": freq}, {"type": "html"}]
+    path = fakes.write(tmp_path, fakes.manifest(pages=pages, stimuli=stimuli))
+    with pytest.raises(ManifestError, match=rf"page 1\.freq: {reason}"):
+        load_manifest(path)
+
+
 def test_a_manifest_of_today_needs_no_edits() -> None:
     pages = [{"type": "paired_comparison", "question": "brighter?"}, {"type": "mushra"}]
     assert manifest_edits({"render": {"fs": 48000}, "pages": pages}) == []

@@ -7,6 +7,7 @@ import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import listening_fakes as fakes
 import numpy as np
@@ -15,8 +16,10 @@ import soundfile
 from scipy import integrate, stats
 
 from tonewood.cli.main import run
+from tonewood.sound.level.loudness import loudness
 from tonewood.support.folder_lock import locked
-from tonewood.workshop.batch.pages import StaircasePage
+from tonewood.workshop.batch.manifest import Stimuli
+from tonewood.workshop.batch.pages import LevelPage, StaircasePage
 from tonewood.workshop.listening import detection, means, power, simulated_power, thresholds
 from tonewood.workshop.listening.answer_file import begin
 from tonewood.workshop.listening.definition import ListeningError
@@ -27,6 +30,8 @@ from tonewood.workshop.listening.plain import _as_level
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.report import write_report
 from tonewood.workshop.listening.results import analyse, write_tables
+from tonewood.workshop.listening.session import Session
+from tonewood.workshop.listening.shown import shown
 
 pytest.importorskip("jinja2")
 
@@ -449,6 +454,24 @@ def test_the_tone_of_the_level_page_is_as_loud_as_the_stimuli_and_loops(
     assert line.argmax() == 1994  # 997 Hz: whole periods in two seconds
     assert np.sqrt(np.sum(np.delete(line, 1994) ** 2)) < 1e-4 * line[1994]
     assert abs(samples[0, 0]) < 1e-6
+
+
+@pytest.mark.parametrize("freq", [50.0, 100.0, 4000.0, 10000.0])
+def test_the_tone_of_the_level_page_is_as_loud_at_any_frequency(freq: float) -> None:
+    """By the meter of BS.1770; of one amplitude 50 Hz has 4.6 LU less than 1 kHz, and 4 kHz 3.3 LU more."""
+    test = SimpleNamespace(manifest=SimpleNamespace(stimuli=Stimuli(channels=2)))
+    page = LevelPage(type="level", freq=freq)
+    samples, fs = soundfile.read(io.BytesIO(tone(test, page)), always_2d=True)  # type: ignore[arg-type]
+    assert loudness(samples, fs)[0] == pytest.approx(-23.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("method", "words"), [("loudest", "as loud as the sounds"), ("none", "their own levels")])
+def test_the_level_page_calls_the_tone_as_loud_as_sounds_only_where_they_have_one_loudness(
+    tmp_path: Path, method: str, words: str
+) -> None:
+    pages = [{"type": "level"}, {"type": "afc", "pairs": {"pluck": ["near", "far"]}}]
+    test = fakes.made(tmp_path, pages, stimuli={"loudness": {"method": method}})
+    assert words in shown(test, Session(test, 1), "en")["notes"][0]
 
 
 def test_power_of_choices_is_that_of_a_test_of_their_share() -> None:
