@@ -31,7 +31,8 @@ from tonewood.physics.coupling.potentials.longitudinal import (
 )
 from tonewood.physics.coupling.potentials.solve import PotentialSolve
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import Injection, State, System
+from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy
+from tonewood.physics.coupling.system import Injection, Readout, State, System
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -250,6 +251,35 @@ def test_kernel_and_twin_agree_under_forces_that_change_from_step_to_step() -> N
 
 def body() -> ModalBasis:
     return ModalBasis.real([2 * np.pi * 110, 2 * np.pi * 235], [9.0, 14.0], {"bridge": [1.6, 2.2]})
+
+
+class Quartic(PotentialEnergy):
+    """V = 2.5e17 y^4 of one mode."""
+
+    sizes, scale, least = (1,), 0.0, 0.0
+
+    def gradient(self, y: Floats) -> tuple[float, Floats]:
+        return float(2.5e17 * y[0] ** 4), 1e18 * y**3
+
+
+def test_kernel_and_twin_agree_where_each_kind_of_potential_acts() -> None:
+    """Each kind ends its own steps: none reflects the psi of another."""
+    components = {n: transverse() for n in ("y", "t")} | {"x": longitudinal(), "body": body()}
+    components["u"] = ModalBasis.real([2 * np.pi * 300], [3.0], {"bridge": [2.0], "pick": [2.0]})
+    shares = {"y": 1.0, "x": 0.3, "t": 1.0, "u": 1.0}
+    ends = [Connection(n, (Term(n, "bridge"), Term("body", "bridge", -a)), Rigid()) for n, a in shares.items()]
+    potentials = [
+        ModalPotential("own", ("u",), lambda bases: Quartic()),
+        GeometricStretch("stretched", ("y",), "x", AXIAL, 5000.0),
+        TensionModulation("modulated", ("t",), AXIAL),
+    ]
+    out = [Readout(n, "displacement", (Term(n, "pick"),)) for n in ("y", "t", "u")]
+    system = System.build(components, ends, out, dt=1 / 48000, potentials=potentials)
+    state = plucked(system, 4e-3, ("y", "t"))
+    free, _ = NumpyStepper(system.with_potentials(["stretched", "modulated"])).run(state.copy(), 120)
+    acting, _ = NumpyStepper(system).run(state.copy(), 120)
+    assert np.abs(acting[:, 2] - free[:, 2]).max() > 0.01 * np.abs(free[:, 2]).max()
+    agree(system, state, 120)
 
 
 @pytest.mark.parametrize("n_along", [None, 20])  # five modes below 22 kHz, or more than one chunk of them
