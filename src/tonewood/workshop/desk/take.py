@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.engine.engine import Engine
@@ -175,7 +174,7 @@ class LeveledTakes:
             score = self._phrase.score(instrument)
             if model is not None:
                 PhraseTake(score, model, self.options, {})
-        except TonewoodError:
+        except Exception:  # of a wrong value, too, which the server reports
             self._phrase.asked = before
             self._phrase.score(instrument)
             raise

@@ -70,19 +70,22 @@ def test_sixteen_checkpoints_and_one_minute_are_kept(take: PhraseTake) -> None:
     assert take.sound()[-1].tolist() == [1.0, 2.0]
 
 
-def test_a_phrase_that_cannot_be_played_leaves_the_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("fault", [ScoreError, ValueError])
+def test_a_phrase_that_cannot_be_played_leaves_the_one_before(
+    monkeypatch: pytest.MonkeyPatch, fault: type[Exception]
+) -> None:
     made: list[Any] = []
 
     def refuse(*given: Any) -> None:
         made.append(given)
-        raise ScoreError("too high")
+        raise fault("too high")
 
     monkeypatch.setattr("tonewood.workshop.desk.take.PhraseTake", refuse)
     scores = iter(("first", "second", "again", "third"))
     phrase: Any = SimpleNamespace(asked={"kind": "chord"}, score=lambda instrument: next(scores))
     takes = LeveledTakes(phrase, "i", "options")  # type: ignore[arg-type]
     takes.gain_db = 5.0
-    with pytest.raises(ScoreError, match="too high"):
+    with pytest.raises(fault, match="too high"):
         takes.choose("notes", "A2", 90.0, "i", "model")  # type: ignore[arg-type]
     assert made == [("second", "model", "options", {})]
     assert (takes.score, takes.gain_db, phrase.asked) == ("first", 5.0, {"kind": "chord"})

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from decimal import Decimal
 from http.server import SimpleHTTPRequestHandler
 from importlib.resources import files
 from pathlib import Path
@@ -169,6 +170,36 @@ def test_no_field_of_jspsych_is_answered_before_it_is_touched() -> None:
     for attribute in ('type="number"', 'name="pain"', 'min="1"', 'max="5"', "required"):
         assert attribute in number
     assert " value=" not in number
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+def test_sliders_of_jspsych_reach_the_right_end_of_every_scale() -> None:
+    """A browser counts steps in decimals: 100 of 0.011000000000000001 are more than 1.1, so that 1.089 was the end."""
+    script = (files("tonewood.workshop.exchange") / "static/tonewood.js").read_text("utf-8")
+    ends = [(0, 1.1), (0, 0.9), (-0.3, 0.6), (1, 100), (0.1, 0.8), (0, 100)]
+    scales = [{"name": f"s{i}", "label": "", "low": low, "high": high} for i, (low, high) in enumerate(ends)]
+    page = {"title": "", "content": "", "scales": scales}
+    step = {"page": 1, "trial": 1, "repetition": 1, "slots": {"A": "x"}}
+    test = {"texts": {}, "pages": [], "courses": [[]]}
+    stubs = f"""
+        const TEST = {json.dumps(test)}, jsPsychModule = {{ ParameterType: {{}} }}, jsPsychSurveyHtmlForm = "form";
+        const put = () => ({{ append() {{}}, setAttribute() {{}}, addEventListener() {{}}, dataset: {{}} }}), made = [];
+        const document = {{ createElement: () => made[made.push(put()) - 1], addEventListener() {{}} }};
+        const location = {{ search: "" }}, initJsPsych = () => ({{ run: () => {{}} }});
+        class Audio {{}}
+    """
+    shown = f"""
+        new TonewoodTrial({{}}).trial(put(), {{ page: {json.dumps(page)}, step: {json.dumps(step)} }});
+        console.log(JSON.stringify(made.filter(one => one.type === "range").map(one => String(one.step))));
+    """
+    done = subprocess.run(
+        ["node", "-e", stubs + script + shown], capture_output=True, text=True, timeout=60, check=True
+    )
+    steps = [Decimal(step) for step in json.loads(done.stdout)]
+    assert len(steps) == len(ends)
+    assert [(Decimal(str(high)) - Decimal(str(low))) / step for (low, high), step in zip(ends, steps, strict=True)] == [
+        100
+    ] * 6
 
 
 @pytest.mark.validate

@@ -42,7 +42,8 @@ class TonewoodTrial {
       sound.onended = () => { heard.add(slot); play.classList.add("heard"); check(); };
       const row = make("div", { className: "row" }, play);
       for (const scale of slot === "reference" ? [] : page.scales) {
-        const step_ = (scale.high - scale.low) / 100;
+        // rounded: 100 steps that are too long by a rounding error would leave the right end out of reach
+        const step_ = Number(((scale.high - scale.low) / 100).toPrecision(12));
         const slider = make("input", { type: "range", min: scale.low, max: scale.high, step: step_, value: (scale.low + scale.high) / 2 });
         slider.setAttribute("aria-label", `${name} ${scale.label}`);
         const output = make("output", {}, "–");
