@@ -12,7 +12,8 @@ tremolo        strokes of the written length; a trill alternates by hammer-ons a
 ornaments      turns and mordents in the first sixteenth of a note, shorter in notes below a quarter
 strum          one string after the other, `STRUM` s apart, or as late as the file says
 slides         one note whose stop moves: `Note.glides`; after a shift slide the string is struck again
-bend, vibrato  controls ``bend`` on a channel of the string's own, with the whammy bar's
+bend, vibrato  controls ``bend`` on a channel of the string's own, with the whammy bar's; the last one
+               holds on tied notes, and on a string that rings
 fermata        `HOLD` times as long, for all parts
 pedal          controllers of the part's channels; notes last until it comes up
 swing          the first of two notes of a value is longer than the second, as `Measure.feel` says
@@ -216,6 +217,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     clock.begin_before(one.at for _, sounding in parts_played for one in sounding if one.at < 0)
     for number, sounding in parts_played:
         following, own_notes = _following(sounding), list[Note]()
+        struck: list[tuple[_Sounding, int, float, int, int]] = []  # channel, begin of the next, range of its notes
         for i, one in enumerate(sounding):
             if not all(_PITCHES[0] <= p <= _PITCHES[1] for p in (one.sign.pitch, one.sign.trill or 0.0)):
                 ignored["note whose pitch is out of range"] += 1
@@ -227,9 +229,17 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
                 channels[key] = len(channels) % 16
                 its_channels[number].append(channels[key])
             channel = channels[key]
-            own_notes += _strokes(one, following.get(i), clock, music.parts[number - 1], channel, strokes)
-            controls += _bends(one, channel, clock, bends)
-        controls += _pedalled(music.parts[number - 1], played, clock, its_channels[number], own_notes, bends)
+            first, then = len(own_notes), following.get(i)
+            own_notes += _strokes(one, then, clock, music.parts[number - 1], channel, strokes)
+            next_begins = math.inf if then is None else clock.seconds(then)
+            struck.append((one, channel, next_begins, first, len(own_notes)))
+        pedals = _pedalled(music.parts[number - 1], played, clock, its_channels[number], own_notes, bends)
+        for one, channel, next_begins, first, last in struck:
+            end = clock.seconds(one.end)
+            if one.sign.string is not None:  # its channel bends no other string
+                end = min(max(end, *(n.time + n.duration for n in own_notes[first:last])), next_begins)
+            controls += _bends(one, end, channel, clock, bends)
+        controls += pedals
         notes += own_notes
         part = music.parts[number - 1]
         programs = {part.program: len(own_notes)} if own_notes else {}
@@ -435,27 +445,42 @@ def _glides(one: _Sounding, begin: float, duration: float, clock: ScoreClock) ->
     return tuple((min(time, duration), steps) for time, steps in out if time >= 0.0)
 
 
-def _bends(one: _Sounding, channel: int, clock: ScoreClock, most: Allowance) -> list[Control]:
-    """Controls of a note's bends, whammy and vibrato, back to 0 at its end."""
+def _held(curve: Curve) -> Curve:
+    """Where a bend has ended, for a tied note without one of its own."""
+    return ((0.0, curve[-1][1]),) if curve and curve[-1][1] else ()
+
+
+def _bends(one: _Sounding, until: float, channel: int, clock: ScoreClock, most: Allowance) -> list[Control]:
+    """Controls of a note's bends, whammy and vibrato; the last bend holds until the note sounds no more.
+
+    until : s, when its string is silent or another note begins on it.
+    """
     out: list[Control] = []
+    bend: Curve = ()
+    bar: Curve = ()
     for i, (at, sign) in enumerate(one.bent):
+        if not sign.tied:  # struck, or a slide to another fret
+            bend, bar = (), ()
+        bend, bar = sign.bend or _held(bend), sign.whammy or _held(bar)
         depth = sum(_DEPTHS.get(name, 0.0) for name in sign.signs)
-        if not (sign.bend or sign.whammy or depth):
+        if not (bend or bar or depth):
             if out:
                 out.append(Control(clock.seconds(at), "bend", 0.0, channel))
             continue
         begin = clock.seconds(max(at, one.at))
         end = clock.seconds(one.bent[i + 1][0] if i + 1 < len(one.bent) else one.end)
-        n = max(math.ceil((end - begin) / _TICK), 1)
+        moves = depth or len(bend) > 1 or len(bar) > 1
+        n = max(math.ceil((end - begin) / _TICK), 1) if moves else 1
         most.take(n)
         for k in range(n):
             share = k / n
-            cents = value_at(sign.bend, share) + value_at(sign.whammy, share)
+            cents = value_at(bend, share) + value_at(bar, share)
             cents += depth * math.sin(math.pi * _VIBRATO * (end - begin) * share) ** 2
             value = float(round(cents))
             if not out or value != out[-1].value:
                 out.append(Control(begin + (end - begin) * share, "bend", value, channel))
-    return [*out, Control(clock.seconds(one.end), "bend", 0.0, channel)] if out else []
+    out = [control for control in out if control.time < until]
+    return [*out, Control(until, "bend", 0.0, channel)] if out else []
 
 
 def _pedalled(

@@ -83,6 +83,21 @@ def test_a_note_that_rings_ends_where_its_string_is_struck_again() -> None:
     assert [n.channel for n in score.notes] == [0, 0, 1, 1]
 
 
+def test_a_string_that_rings_stays_bent_until_it_is_struck_again_or_silent() -> None:
+    bent = w(0, 1, string=3, bend=((0.0, 200.0),), signs=("let_ring",))
+    assert bends(play(bent)) == [(0.0, 200.0), (9.0, 0.0)]
+    assert bends(play(bent, w(5, 1, 62, string=3))) == [(0.0, 200.0), (5.0, 0.0)]
+    pedals = [(0, F(0), 0.0, "cc64", 1.0), (0, F(4), 0.0, "cc64", 0.0)]
+    assert bends(play(replace(bent, signs=()), w(0, 6, 65, string=2), pedals=pedals)) == [(0.0, 200.0), (4.0, 0.0)]
+    # another voice strikes the string while it is still written
+    assert bends(play(w(0, 4, string=3, bend=((0.0, 0.0), (0.5, 0.0), (0.5, 100.0))), w(1, 1, 62, string=3))) == [
+        (0.0, 0.0),
+        (1.0, 0.0),
+    ]
+    # without a string the channel is that of the part's other notes
+    assert bends(play(replace(bent, string=None))) == [(0.0, 200.0), (1.0, 0.0)]
+
+
 def test_stops_count_from_the_nut_and_programs_from_the_part() -> None:
     (one,) = play(w(0, 1, string=2, fret=3), capo=2, program=25, n_drums=4).notes
     assert (one.stop, one.program, one.partial) == (5.0, 25, None)
@@ -268,9 +283,18 @@ def test_a_vibrato_is_a_squared_sine_of_5_5_hz(sign: str, depth: float) -> None:
     assert rows == [*heard, (1.5, 0.0)]
 
 
-def test_a_tied_note_ends_the_bend_of_the_first_or_has_its_own() -> None:
+def test_a_tied_note_keeps_the_bend_of_the_first_or_has_its_own() -> None:
     first = w(0, 1, bend=((0.0, 100.0),))
-    assert bends(play(first, w(1, 1, tied=True))) == [(0.0, 100.0), (1.0, 0.0), (2.0, 0.0)]
+    assert bends(play(first, w(1, 1, tied=True))) == [(0.0, 100.0), (2.0, 0.0)]
+    assert bends(play(replace(first, whammy=((0.0, -30.0),)), w(1, 1, tied=True))) == [(0.0, 70.0), (2.0, 0.0)]
+    moved = play(first, w(1, 1, tied=True, whammy=((0.0, 0.0), (1.0, -50.0))), w(2, 1, tied=True))
+    assert [v for t, v in bends(moved) if t >= 2] == [50.0, 0.0]
+    released = w(0, 1, bend=((0.0, 100.0), (1.0, 0.0)))
+    assert bends(play(released, w(1, 1, tied=True)))[-2:] == [(1.0, 0.0), (2.0, 0.0)]
+    trembling = [v for _, v in bends(play(first, w(1, 1, tied=True, signs=("vibrato",))))]
+    assert (min(trembling[:-1]), max(trembling)) == (100.0, 135.0)
+    slid = play(replace(first, string=2), w(1, 1, 62.0, string=2, arrives="legato"))
+    assert bends(slid) == [(0.0, 100.0), (1.0, 0.0), (2.0, 0.0)]
     second = w(1, 1, tied=True, bend=((0.0, 40.0),))
     assert bends(play(first, second)) == [(0.0, 100.0), (1.0, 40.0), (2.0, 0.0)]
     assert bends(play(w(0, 1), second)) == [(1.0, 40.0), (2.0, 0.0)]
