@@ -267,6 +267,8 @@ def _sounding(
     """Notes with their times, ties and slides joined."""
     out: list[_Sounding] = []
     latest: dict[tuple[int | None, float], _Sounding] = {}
+    #: the same by their end, too: two voices may hold one pitch, and a tie goes on where its own note ends
+    ending: dict[tuple[int | None, float, Fraction], _Sounding] = {}
     on_string: dict[int, _Sounding] = {}
     for i, start in zip(played, starts, strict=True):
         signs = part.measures[i] if i < len(part.measures) else []
@@ -276,11 +278,12 @@ def _sounding(
             at, end = _swung(sign, feel)
             at, end = start + at, start + end
             key = sign.string, sign.pitch
-            before = latest.get(key)
+            before = ending.get((*key, at)) or latest.get(key)
             if music.tablature and sign.string is not None:
                 before = on_string.get(sign.string)  # a harmonic's sound goes on where the tied note is none
             if sign.tied and before is not None and _reaches(before, at, i, music.tablature):
-                before.end, before.measure = max(before.end, end), i  # another voice may hold this pitch longer
+                before.end, before.measure = max(before.end, end), i
+                ending[*key, before.end] = before
                 before.bent.append((at, sign))
                 continue
             last = on_string.get(sign.string) if sign.string is not None else None
@@ -291,7 +294,7 @@ def _sounding(
                     last.bent.append((at, sign))
                     latest[key] = last
                     continue
-            one = latest[key] = _Sounding(at, end, sign, [(at, sign)], i)
+            one = latest[key] = ending[*key, end] = _Sounding(at, end, sign, [(at, sign)], i)
             if sign.string is not None:
                 on_string[sign.string] = one
             out.append(one)

@@ -283,6 +283,14 @@ def test_a_vibrato_is_a_squared_sine_of_5_5_hz(sign: str, depth: float) -> None:
     assert rows == [*heard, (1.5, 0.0)]
 
 
+def test_a_tie_goes_on_where_its_own_note_ends_beside_another_voice_of_its_pitch() -> None:
+    # of a half note tied to a quarter, beside a shorter and a longer one of another voice
+    shorter = [w(0, 2), w(1, 0.5), w(2, 1, tied=True), w(3, 1, tied=True)]
+    assert spans(play(*shorter)) == [(0.0, 4.0, 60.0), (1.0, 0.5, 60.0)]
+    longer = [w(0, 2), w(1, 5), w(2, 1, tied=True), w(3, 1, tied=True)]
+    assert spans(play(*longer)) == [(0.0, 4.0, 60.0), (1.0, 5.0, 60.0)]
+
+
 def test_a_tied_note_keeps_the_bend_of_the_first_or_has_its_own() -> None:
     first = w(0, 1, bend=((0.0, 100.0),))
     assert bends(play(first, w(1, 1, tied=True))) == [(0.0, 100.0), (2.0, 0.0)]
