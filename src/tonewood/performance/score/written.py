@@ -70,6 +70,8 @@ _ORNAMENTS = {
 }
 #: semitones to the next step of C major, or its neighbour on a black key, up and down from each pitch class
 _STEP_UP, _STEP_DOWN = (2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 1, 1), (1,) * 12
+#: in the place of a string: that of notes without one that are bent
+_BENT = -1
 #: semitones of a slide into or out of a note, and the most s and the share of the note that it takes
 _SLIDE, _SLIDE_TIME, _SLIDE_SHARE = 2.0, 0.15, 0.4
 _VELOCITIES = {"accent": 16, "marcato": 28, "ghost": -24}
@@ -225,7 +227,9 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
             if not 0.0 <= clock.seconds(one.at) <= clock.seconds(one.end) <= MAX_TIME:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
-            if (key := (number, one.sign.string or 0)) not in channels:
+            # a note without a string is bent on a channel apart from the part's other notes
+            own = one.sign.string or (_BENT if any(map(_is_bent, (sign for _, sign in one.bent))) else 0)
+            if (key := (number, own)) not in channels:
                 channels[key] = len(channels) % 16
                 its_channels[number].append(channels[key])
             channel = channels[key]
@@ -446,6 +450,10 @@ def _glides(one: _Sounding, begin: float, duration: float, clock: ScoreClock) ->
         down = -min(_SLIDE, sign.fret + reached) if sign.fret is not None else -_SLIDE
         out.append((duration, reached + (_SLIDE if "out_up" in slides else down)))
     return tuple((min(time, duration), steps) for time, steps in out if time >= 0.0)
+
+
+def _is_bent(sign: WrittenNote) -> bool:
+    return bool(sign.bend or sign.whammy or not _DEPTHS.keys().isdisjoint(sign.signs))
 
 
 def _held(curve: Curve) -> Curve:

@@ -283,6 +283,16 @@ def test_a_vibrato_is_a_squared_sine_of_5_5_hz(sign: str, depth: float) -> None:
     assert rows == [*heard, (1.5, 0.0)]
 
 
+@pytest.mark.parametrize("bent", [{"bend": ((0.0, 200.0),)}, {"whammy": ((0.0, 200.0),)}, {"signs": ("vibrato",)}])
+def test_a_bent_note_without_a_string_bends_no_other_note(bent: dict[str, Any]) -> None:
+    score = play(w(0, 2, 64, **bent), w(0, 2, 67), w(1, 1, 71))
+    by_pitch = {note.note: note.channel for note in score.notes}
+    assert by_pitch[67.0] == by_pitch[71.0] != by_pitch[64.0]
+    assert {c.channel for c in score.controls} == {by_pitch[64.0]}
+    tied = play(w(0, 1, 64), w(0, 2, 67), w(1, 1, 64, tied=True, **bent))
+    assert {c.channel for c in tied.controls}.isdisjoint({n.channel for n in tied.notes if n.note == 67.0})
+
+
 def test_a_tie_goes_on_where_its_own_note_ends_beside_another_voice_of_its_pitch() -> None:
     # of a half note tied to a quarter, beside a shorter and a longer one of another voice
     shorter = [w(0, 2), w(1, 0.5), w(2, 1, tied=True), w(3, 1, tied=True)]
