@@ -70,7 +70,7 @@ _ORNAMENTS = {
 }
 #: semitones to the next step of C major, or its neighbour on a black key, up and down from each pitch class
 _STEP_UP, _STEP_DOWN = (2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 1, 1), (1,) * 12
-#: in the place of a string: that of notes without one that are bent
+#: in the place of a string: that of notes without one that are bent beside others
 _BENT = -1
 #: semitones of a slide into or out of a note, and the most s and the share of the note that it takes
 _SLIDE, _SLIDE_TIME, _SLIDE_SHARE = 2.0, 0.15, 0.4
@@ -218,7 +218,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     ]
     clock.begin_before(one.at for _, sounding in parts_played for one in sounding if one.at < 0)
     for number, sounding in parts_played:
-        following, own_notes = _following(sounding), list[Note]()
+        following, apart, own_notes = _following(sounding), _bent_beside_others(sounding), list[Note]()
         struck: list[tuple[_Sounding, int, float, int, int]] = []  # channel, begin of the next, range of its notes
         for i, one in enumerate(sounding):
             if not all(_PITCHES[0] <= p <= _PITCHES[1] for p in (one.sign.pitch, one.sign.trill or 0.0)):
@@ -227,9 +227,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
             if not 0.0 <= clock.seconds(one.at) <= clock.seconds(one.end) <= MAX_TIME:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
-            # a note without a string is bent on a channel apart from the part's other notes
-            own = one.sign.string or (_BENT if any(map(_is_bent, (sign for _, sign in one.bent))) else 0)
-            if (key := (number, own)) not in channels:
+            if (key := (number, one.sign.string or (_BENT if i in apart else 0))) not in channels:
                 channels[key] = len(channels) % 16
                 its_channels[number].append(channels[key])
             channel = channels[key]
@@ -367,6 +365,19 @@ def _following(sounding: Sequence[_Sounding]) -> dict[int, Fraction]:
     return out
 
 
+def _bent_beside_others(sounding: Sequence[_Sounding]) -> set[int]:
+    """Indices of notes without a string that are bent while others sound: their channel bends none of those."""
+    out: set[int] = set()
+    until = Fraction(0)  # of the notes before
+    for i, one in enumerate(sounding):
+        beside = until > one.at or (i + 1 < len(sounding) and sounding[i + 1].at < one.end)
+        bent = any(s.bend or s.whammy or not _DEPTHS.keys().isdisjoint(s.signs) for _, s in one.bent)
+        if one.sign.string is None and beside and bent:
+            out.add(i)
+        until = max(until, one.end)
+    return out
+
+
 def _strokes(
     one: _Sounding, following: Fraction | None, clock: ScoreClock, part: WrittenPart, channel: int, most: Allowance
 ) -> Iterator[Note]:
@@ -450,10 +461,6 @@ def _glides(one: _Sounding, begin: float, duration: float, clock: ScoreClock) ->
         down = -min(_SLIDE, sign.fret + reached) if sign.fret is not None else -_SLIDE
         out.append((duration, reached + (_SLIDE if "out_up" in slides else down)))
     return tuple((min(time, duration), steps) for time, steps in out if time >= 0.0)
-
-
-def _is_bent(sign: WrittenNote) -> bool:
-    return bool(sign.bend or sign.whammy or not _DEPTHS.keys().isdisjoint(sign.signs))
 
 
 def _held(curve: Curve) -> Curve:

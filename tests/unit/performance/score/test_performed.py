@@ -289,6 +289,9 @@ def test_a_bent_note_without_a_string_bends_no_other_note(bent: dict[str, Any]) 
     by_pitch = {note.note: note.channel for note in score.notes}
     assert by_pitch[67.0] == by_pitch[71.0] != by_pitch[64.0]
     assert {c.channel for c in score.controls} == {by_pitch[64.0]}
+    # a melody keeps its channel
+    alone = play(w(0, 1, 64, **bent), w(1, 1, 67), w(2, 1, 64, **bent))
+    assert {n.channel for n in alone.notes} | {c.channel for c in alone.controls} == {0}
     tied = play(w(0, 1, 64), w(0, 2, 67), w(1, 1, 64, tied=True, **bent))
     assert {c.channel for c in tied.controls}.isdisjoint({n.channel for n in tied.notes if n.note == 67.0})
 
