@@ -37,7 +37,8 @@ from operator import itemgetter
 from pathlib import Path
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.bend_curves import Curve, value_at
+from tonewood.performance.score.bend_controls import VIBRATO_DEPTHS, bend_controls
+from tonewood.performance.score.bend_curves import Curve
 from tonewood.performance.score.limits import MAX_CONTROLS, MAX_NOTES, MAX_TIME, Allowance
 from tonewood.performance.score.note import Control, Note, Score, ScorePart
 from tonewood.performance.score.score_clock import MOST_TEMPOS, TEMPOS, ScoreClock, near
@@ -47,10 +48,6 @@ from tonewood.support.text_files import one_line
 
 RINGS, DEAD, STRUM = 8.0, 0.05, 0.012
 GRACE = Fraction(1, 8)
-#: Hz of a vibrato, and s between two of its controls and of a bend's
-_VIBRATO, _TICK = 5.5, 0.02
-#: cents of vibrato by sign
-_DEPTHS = {"vibrato": 35.0, "wide_vibrato": 80.0}
 #: notes that a grace note may be compared with in all
 _MOST_COMPARED = 1_000_000
 #: measures of all parts
@@ -76,7 +73,7 @@ _BENT = -1
 _SLIDE, _SLIDE_TIME, _SLIDE_SHARE = 2.0, 0.15, 0.4
 _VELOCITIES = {"accent": 16, "marcato": 28, "ghost": -24}
 #: signs that are played here; all others become marks
-_PLAYED = {"let_ring", "staccato", "dead", *_DEPTHS, *_VELOCITIES, *_ORNAMENTS}
+_PLAYED = {"let_ring", "staccato", "dead", *VIBRATO_DEPTHS, *_VELOCITIES, *_ORNAMENTS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +237,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
             end = clock.seconds(one.end)
             if one.sign.string is not None:  # its channel bends no other string
                 end = min(max(end, *(n.time + n.duration for n in own_notes[first:last])), next_begins)
-            controls += _bends(one, end, channel, clock, bends)
+            controls += bend_controls(one.bent, one.at, one.end, end, channel, clock, bends)
         controls += pedals
         notes += own_notes
         part = music.parts[number - 1]
@@ -371,7 +368,7 @@ def _bent_beside_others(sounding: Sequence[_Sounding]) -> set[int]:
     until = Fraction(0)  # of the notes before
     for i, one in enumerate(sounding):
         beside = until > one.at or (i + 1 < len(sounding) and sounding[i + 1].at < one.end)
-        bent = any(s.bend or s.whammy or not _DEPTHS.keys().isdisjoint(s.signs) for _, s in one.bent)
+        bent = any(s.bend or s.whammy or not VIBRATO_DEPTHS.keys().isdisjoint(s.signs) for _, s in one.bent)
         if one.sign.string is None and beside and bent:
             out.add(i)
         until = max(until, one.end)
@@ -461,44 +458,6 @@ def _glides(one: _Sounding, begin: float, duration: float, clock: ScoreClock) ->
         down = -min(_SLIDE, sign.fret + reached) if sign.fret is not None else -_SLIDE
         out.append((duration, reached + (_SLIDE if "out_up" in slides else down)))
     return tuple((min(time, duration), steps) for time, steps in out if time >= 0.0)
-
-
-def _held(curve: Curve) -> Curve:
-    """Where a bend has ended, for a tied note without one of its own."""
-    return ((0.0, curve[-1][1]),) if curve and curve[-1][1] else ()
-
-
-def _bends(one: _Sounding, until: float, channel: int, clock: ScoreClock, most: Allowance) -> list[Control]:
-    """Controls of a note's bends, whammy and vibrato; the last bend holds until the note sounds no more.
-
-    until : s, when its string is silent or another note begins on it.
-    """
-    out: list[Control] = []
-    bend: Curve = ()
-    bar: Curve = ()
-    for i, (at, sign) in enumerate(one.bent):
-        if not sign.tied:  # struck, or a slide to another fret
-            bend, bar = (), ()
-        bend, bar = sign.bend or _held(bend), sign.whammy or _held(bar)
-        depth = sum(_DEPTHS.get(name, 0.0) for name in sign.signs)
-        if not (bend or bar or depth):
-            if out:
-                out.append(Control(clock.seconds(at), "bend", 0.0, channel))
-            continue
-        begin = clock.seconds(max(at, one.at))
-        end = clock.seconds(one.bent[i + 1][0] if i + 1 < len(one.bent) else one.end)
-        moves = depth or len(bend) > 1 or len(bar) > 1
-        n = max(math.ceil((end - begin) / _TICK), 1) if moves else 1
-        most.take(n)
-        for k in range(n):
-            share = k / n
-            cents = value_at(bend, share) + value_at(bar, share)
-            cents += depth * math.sin(math.pi * _VIBRATO * (end - begin) * share) ** 2
-            value = float(round(cents))
-            if not out or value != out[-1].value:
-                out.append(Control(begin + (end - begin) * share, "bend", value, channel))
-    out = [control for control in out if control.time < until]
-    return [*out, Control(until, "bend", 0.0, channel)] if out else []
 
 
 def _pedalled(
